@@ -21,7 +21,7 @@ cmake -S "$source" -B "$work/build" -G Ninja -DCMAKE_BUILD_TYPE=Release -DCMAKE_
 grep -q 'CPU_USE_LLD_LINK: ON' "$work/configured"  # else it would need ld
 ninja -C "$work/build" install
 
-version=$(sed -n 's/^Version: //p' "$work"/tree/lib*/pkgconfig/pocl.pc "$work"/tree/lib*/*/pkgconfig/pocl.pc 2>/dev/null | head -1)
+version=$(sed -n 's/^Version: \([0-9.]*\).*/\1/p' "$(find "$work/tree" -name pocl.pc)")  # without "-pre main-0-g..."
 stage=$work/wheel
 mkdir -p "$stage/pyopencl/.libs" "$stage/pyopencl/share" "$stage/pocl_in_process-$version.dist-info"
 cp -L "$(find "$work/tree" -name 'libpocl.so' | head -1)" "$stage/pyopencl/.libs/"
@@ -35,7 +35,8 @@ python3 -m venv "$work/venv"
 "$work/venv/bin/auditwheel" repair --wheel-dir "$out" "$work"/pocl_in_process-*.whl
 # no linker in sight: a kernel must run
 "$work/venv/bin/pip" install --quiet pyopencl numpy "$out"/pocl_in_process-*.whl
-env -i PATH="$work/none" "$work/venv/bin/python" - <<'PYTHON'
+mkdir "$work/none"  # nor another PoCL: the loader would find the system's
+env -i PATH="$work/none" OCL_ICD_VENDORS="$work/none" "$work/venv/bin/python" - <<'PYTHON'
 import numpy as np
 import pyopencl as cl
 

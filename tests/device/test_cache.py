@@ -189,6 +189,8 @@ def test_disk_space_and_the_linker_are_tested_before_a_build(tmp_path: Path, mon
     linker.unlink()
     with pytest.raises(DeviceError, match="none on PATH"):
         kernels.require_room()
+    kernels.needs_linker = False
+    kernels.require_room()
     monkeypatch.undo()
     kernels.folder = tmp_path / "gone"
     with pytest.raises(DeviceError, match="no room"):

@@ -8,12 +8,14 @@ import shutil
 import subprocess
 import sys
 import time
+from functools import lru_cache
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from clvol.base.errors import DeviceError
-from clvol.device import Device, opencl, probe
+from clvol.device import Device, driver, opencl, probe
 from clvol.device.probe import Verdict
 from clvol.device.runtimes import intel
 
@@ -195,3 +197,23 @@ def test_few_verdicts_are_stored(notes: Path, monkeypatch: pytest.MonkeyPatch) -
     found = list(notes.glob("probe-*.json"))
     assert len(found) == 16
     assert all(json.loads(note.read_text())["devices"] == {"a": ""} for note in found)
+
+
+def test_pocl_needs_no_linker_where_a_trial_worked_without(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+    """PoCL 3.0 aborts where there is none, 7.1 leaves zeros, and later ones link in their own process."""
+    kernels = SimpleNamespace(needs_linker=True)
+    monkeypatch.setattr(Device, "is_pocl", True)
+    monkeypatch.setattr(driver, "kernel_cache", lambda: kernels)
+    monkeypatch.setattr(shutil, "which", lambda _: None)
+    for verdict, needs in ((Verdict(), True), (Verdict(devices={probe.identity(device.handle): ""}), False)):
+        monkeypatch.setattr(opencl, "_verdict", lru_cache(lambda verdict=verdict: verdict))
+        assert Device(device.handle).fault == ""
+        assert kernels.needs_linker is needs
+
+
+def test_a_kernel_that_leaves_no_result_fails_its_trial(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(probe, "_TRIAL", probe._TRIAL.replace("a[0] = 1;", ""))
+    failures: dict[int, str] = {}
+    probe._run(0, (), failures)
+    assert set(failures.values()) == {"failed: a kernel ran without a result"}
+    assert device is not None

@@ -437,8 +437,8 @@ def test_a_build_disturbed_by_a_signal_is_repeated(device: Device, monkeypatch: 
         return build(self, *given, **options)
 
     monkeypatch.setattr(cl.Program, "build", hindered)
-    if not device.is_pocl:
-        pytest.skip("other runtimes build otherwise")
+    if not (device.is_pocl and device.has_images):
+        pytest.skip("other runtimes build otherwise, and PoCL 7.1 builds no kernel of images")
     made = device.build("base/sampler.cl", {"COORD_DOUBLE": 0, "SOME": 7})
     assert len(calls) == 2
     assert made.kernel("sample_ramp") is not None

@@ -803,7 +803,7 @@ def test_without_matplotlib_only_figure_6_works(monkeypatch: pytest.MonkeyPatch,
     monkeypatch.setattr(builtins, "__import__", without)
     for name, kind in figures.FIGURES.items():
         if kind.plotted:
-            with pytest.raises(MissingDependencyError, match=r"figures need matplotlib.*pip install clvol\[figures\]"):
+            with pytest.raises(MissingDependencyError, match=r'figures need matplotlib.*pip install "clvol\[figures\]"'):
                 figures.draw(name)
     drawing = figures.draw("6", samples=8, pixels=8, filters=("linear",), device=device)
     assert isinstance(drawing.figure, np.ndarray)

@@ -63,7 +63,7 @@ def test_damaged_czi(czi: Path, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("suffix", "command"),
-    [(".czi", r"clvol\[bioio\]$"), (".lif", r"clvol\[bioio\] bioio-lif"), (".ND2", "bioio-nd2"), (".vsi", "bioio-bioformats")],
+    [(".czi", r'"clvol\[bioio\]"$'), (".lif", r'"clvol\[bioio\]" bioio-lif'), (".ND2", "bioio-nd2"), (".vsi", "bioio-bioformats")],
 )
 def test_missing_readers_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suffix: str, command: str) -> None:
     found = bioio.find_spec

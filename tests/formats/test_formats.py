@@ -1155,9 +1155,9 @@ def test_missing_extras(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, module:
     if suffix.startswith(".nii"):  # read without any
         np.testing.assert_array_equal(formats.read(tmp_path / f"v{suffix}").data.ravel(), np.arange(24))
     else:
-        with pytest.raises(MissingDependencyError, match=rf"pip install clvol\[{extra}\]"):
+        with pytest.raises(MissingDependencyError, match=rf'pip install "clvol\[{extra}\]"'):
             formats.read(tmp_path / f"v{suffix}", trusted=True)
-    with pytest.raises(MissingDependencyError, match=rf"pip install clvol\[{extra}\]"):
+    with pytest.raises(MissingDependencyError, match=rf'pip install "clvol\[{extra}\]"'):
         formats.write(samples("u1"), tmp_path / f"w{suffix}")
     if module == "SimpleITK":
         monkeypatch.setitem(sys.modules, "pydicom", None)

@@ -383,7 +383,7 @@ def test_damaged_files_raise(tmp_path: Path) -> None:
 def test_without_h5py(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "v.h5").write_bytes(b"")
     monkeypatch.setitem(sys.modules, "h5py", None)
-    with pytest.raises(MissingDependencyError, match=r"pip install clvol\[hdf5\]"):
+    with pytest.raises(MissingDependencyError, match=r'pip install "clvol\[hdf5\]"'):
         clvol.read(tmp_path / "v.h5", trusted=True)
     with pytest.raises(ClvolError):
         formats.series_of(tmp_path / "v.h5", trusted=True)

@@ -202,7 +202,7 @@ def test_without_its_library_the_extra_is_named(monkeypatch: pytest.MonkeyPatch)
     for name in ("s3", "s3a"):
         monkeypatch.delitem(known, name, raising=False)
     monkeypatch.setitem(sys.modules, "s3fs", None)
-    with pytest.raises(MissingDependencyError, match=r"s3://bucket/v\.zarr needs .*pip install clvol\[s3\]"):
+    with pytest.raises(MissingDependencyError, match=r's3://bucket/v\.zarr needs .*pip install "clvol\[s3\]"'):
         clvol.open("s3://bucket/v.zarr")
     with pytest.raises(ClvolError, match=r"nowhere"):
         clvol.open("nowhere://v.zarr")

@@ -150,5 +150,5 @@ def test_without_vtk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "vtkmodules.vtkIOCore", None)
     np.testing.assert_array_equal(clvol.read(tmp_path / "v.vti").data, DATA)
     written(tmp_path / "v.vti", compressor="LZ4", a=DATA)
-    with pytest.raises(MissingDependencyError, match=r"pip install clvol\[vtk\]"):
+    with pytest.raises(MissingDependencyError, match=r'pip install "clvol\[vtk\]"'):
         clvol.read(tmp_path / "v.vti", trusted=True)

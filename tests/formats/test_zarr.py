@@ -254,5 +254,5 @@ def test_damaged_stores_raise(tmp_path: Path) -> None:
 def test_without_zarr(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "zarr.json").write_text("{}")
     monkeypatch.setitem(__import__("sys").modules, "zarr", None)
-    with pytest.raises(MissingDependencyError, match=r"pip install clvol\[microscopy\]"):
+    with pytest.raises(MissingDependencyError, match=r'pip install "clvol\[microscopy\]"'):
         clvol.read(tmp_path, trusted=True)

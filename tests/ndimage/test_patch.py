@@ -233,7 +233,7 @@ from beside import zoom
 print(__name__, sys.argv, sys.path[0], __file__, zoom.__wrapped__.__module__)
 print(sys.modules["__main__"].zoom is zoom, zoom([[1.0, 2], [3, 4]], 2, order=1).shape)
 x: "not evaluated" = 1
-print(__annotations__)
+print(sys.modules["__main__"].__annotations__)
 """,
         encoding="utf-8",
     )

@@ -315,9 +315,9 @@ def test_furniture_is_for_colors_and_for_whole_pictures() -> None:
 
 def test_without_matplotlib_an_error_names_the_extra(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)
-    with pytest.raises(MissingDependencyError, match=r"pip install clvol\[figures\]"):
+    with pytest.raises(MissingDependencyError, match=r'pip install "clvol\[figures\]"'):
         clvol.render(volume(), size=SIZE, box=True)
-    with pytest.raises(MissingDependencyError, match=r"pip install clvol\[figures\]"):
+    with pytest.raises(MissingDependencyError, match=r'pip install "clvol\[figures\]"'):
         clvol.save(np.zeros((4, 4)), tmp_path / "a.pdf")
     assert not list(tmp_path.iterdir())
     clvol.render(volume(), size=(20, 20)).save(tmp_path / "a.png")

@@ -106,7 +106,7 @@ def test_transparency_is_black_in_videos_and_kept_in_a_zip(tmp_path: Path) -> No
 def test_without_an_encoder_the_error_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(movies.importlib.util, "find_spec", lambda _: None)  # type: ignore[attr-defined]
     for form in ("mp4", "webm"):
-        with pytest.raises(MissingDependencyError, match=r"pip install clvol\[movie\]"):
+        with pytest.raises(MissingDependencyError, match=r'pip install "clvol\[movie\]"'):
             movies.require_encoder(form)
     movies.require_encoder("gif")
     with pytest.raises(OptionError, match="format must be one of gif, webp, mp4, webm, zip; got 'avi'"):

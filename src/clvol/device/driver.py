@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import atexit
 import os
+import shutil
 import threading
 from abc import ABC, abstractmethod
 from functools import cached_property
@@ -11,7 +12,7 @@ from types import TracebackType
 from typing import Any, TypeVar
 
 from clvol.base.errors import ClvolError, DeviceError, OutOfMemoryError
-from clvol.device.opencl import kernel_cache, opencl, why_not
+from clvol.device.opencl import kernel_cache, opencl, why_not, works
 from clvol.device.runtimes import processor
 
 __all__ = ["Driver", "Once", "require_unforked"]
@@ -150,6 +151,9 @@ class Driver(Identity, ABC):
     def fault(self) -> str:
         """Why a trial in another process found the device unusable; "" if it is usable."""
         why = why_not(self.handle)
+        kernels = kernel_cache() if self.is_pocl and shutil.which("ld") is None and works(self.handle) else None
+        if kernels is not None:
+            kernels.needs_linker = False  # the trial had none
         if not why:
             return ""
         if self.is_pocl:

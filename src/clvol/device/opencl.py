@@ -16,7 +16,7 @@ from clvol.device import probe
 from clvol.device.runtimes import intel
 from clvol.device.runtimes.pocl import KernelCache, open_cache
 
-__all__ = ["INSTALL", "kept_out", "kernel_cache", "opencl", "why_not"]
+__all__ = ["INSTALL", "kept_out", "kernel_cache", "opencl", "why_not", "works"]
 
 _WITHOUT_GPU = {
     "linux": (
@@ -66,6 +66,11 @@ def why_not(handle: Any) -> str:
             probe.forget()  # the driver has changed since
             _verdict.cache_clear()
         return _verdict().devices.get(name, "")
+
+
+def works(handle: Any) -> bool:
+    """Whether a kernel of a device gave its result in a trial; False also if there was none."""
+    return not why_not(handle) and probe.identity(handle) in _verdict().devices
 
 
 def _loaded() -> Any:
