@@ -547,6 +547,8 @@ def test_errors_are_reported_and_the_session_continues(client: Client) -> None:
         client.session.receive(message)  # type: ignore[arg-type]  # what clients send
         status, _ = client.wait(lambda m: m["type"] == "status" and m["kind"] == "error")
         assert says in status["text"]
+        if isinstance(message, dict) and message["type"] == "do":
+            assert says in client.of("reply")[0]["error"]
     # what only the picture rejects: one so wide that float32 misses the rays
     client.forget()
     client.set(camera__target=[0, 0, 0], camera__radius=1e9, mode="isosurface")

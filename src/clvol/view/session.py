@@ -265,10 +265,9 @@ class Session:
         self._updates.state()
 
     def _do(self, request: Request) -> None:
-        act = actions.action_of(request, FILES)
         answer = {"type": "reply", "id": request.id, "what": request.what}
         try:
-            if act is None:
+            if (act := actions.action_of(request, FILES)) is None:
                 self._post.jobs.start(answer, FILES[request.what](self._parts, request))
                 return
             more, data = act(self._parts, request)

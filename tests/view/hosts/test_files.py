@@ -117,6 +117,8 @@ def test_what_a_page_sends_is_shown_and_does_not_stay(served: tuple[Serving, Vie
             ("upload?name=-parts.nii.gz", data, AS_FILE, 400, "must be plain"),
             ("upload", data, AS_FILE, 400, "must be plain"),
             ("upload?name=parts.nii.gz", data, {"Content-Type": "text/plain"}, 415, "must be sent as"),
+            ("upload?name=parts.nii.gz", data, AS_FILE | {"Content-Encoding": "gzip"}, 415, "without a coding"),
+            ("upload?name=parts.raw", data, AS_FILE, 400, "must be plain"),
             ("upload?name=parts.nii.gz", bytes((1 << 20) + 1), AS_FILE, 413, "at most 1 MiB"),
             ("upload?name=image.npy", npy(np.zeros((4, 4))), AS_FILE, 422, ""),
         ):

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from clvol.base.errors import ClvolError, DataError, OptionError
-from clvol.formats import read_all
+from clvol.formats import raw, read_all
 from clvol.formats.guarded.limits import MORE
 from clvol.formats.table import FORMATS
 from clvol.view.background import started
@@ -25,7 +25,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Files"]
 
-_SUFFIXES = tuple(sorted({suffix for row in FORMATS for suffix in row.suffixes}))
+_SUFFIXES = tuple(sorted({suffix for row in FORMATS if row.read is not raw.read for suffix in row.suffixes}))
+"""Not those of raw samples, which are a volume with a shape alone, and a page has none to give."""
 _LISTED = 500  # files
 _VISITED = 20_000  # entries of folders that are looked at
 _DEEP = 4  # folders below the first
@@ -69,8 +70,8 @@ class Files:
         name = request.query.get("name", "")
         if not _NAME.fullmatch(name) or not name.lower().endswith(_SUFFIXES):
             raise Refused(400, f"the name of a file must be plain and end in one of {' '.join(_SUFFIXES)}; got {name[:80]!r}")
-        if request.headers.get("Content-Type") != _SENT_AS:
-            raise Refused(415, f"a file must be sent as {_SENT_AS}")
+        if request.headers.get("Content-Type") != _SENT_AS or "Content-Encoding" in request.headers:
+            raise Refused(415, f"a file must be sent as {_SENT_AS}, without a coding of its own")
         length, most = request.content_length, self._limits.upload
         if length is None:
             raise Refused(411, "the length of a file must be said first")
