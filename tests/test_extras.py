@@ -26,3 +26,10 @@ def test_a_missing_package_is_named_with_its_extra(missing: str, code: str) -> N
     done = subprocess.run([sys.executable, "-c", hidden], capture_output=True, encoding="utf-8", timeout=60, check=False)
     assert done.stderr.strip().splitlines()[-1].endswith(f'pip install "clvol[{missing}]"'), done.stderr
     assert "MissingDependencyError" in done.stderr
+
+
+def test_the_command_for_nnunet_names_the_extra_in_one_line() -> None:
+    hidden = "import sys, runpy; sys.modules['nnunetv2'] = None; runpy.run_module('clvol.nnunet', run_name='__main__')"
+    done = subprocess.run([sys.executable, "-c", hidden], capture_output=True, encoding="utf-8", timeout=60, check=False)
+    assert done.returncode == 1
+    assert done.stderr == 'python -m clvol.nnunet: clvol.nnunet.install needs nnU-Net: pip install "clvol[nnunet]"\n'

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 
 from clvol.base import memory
 from clvol.base.checks import flag, number, several, whole
-from clvol.base.errors import DataError, MissingDependencyError, OptionError
+from clvol.base.errors import ClvolError, DataError, MissingDependencyError, OptionError
 from clvol.base.files import staged
 from clvol.base.progress import Progress, part_of
 from clvol.device import Device, as_device
@@ -348,4 +349,7 @@ def _largest(
 
 
 if __name__ == "__main__":
-    print(install())
+    try:
+        print(install())
+    except ClvolError as error:
+        sys.exit(f"python -m clvol.nnunet: {error}")

@@ -1137,6 +1137,8 @@ def test_doctor_lists_extras(clvol_command: Command, monkeypatch: pytest.MonkeyP
     assert 'pip install "clvol[medical]"' in done.out
     assert 'pip install "clvol[microscopy]"' in done.out
     assert 'pip install "clvol[figures]"' in done.out
+    lines = [line for line in done.out.splitlines() if "(optional)" in line]
+    assert [line for line in lines if "(optional): for " not in line] == []  # each says what for
 
 
 def test_presets_are_listed(clvol_command: Command) -> None:

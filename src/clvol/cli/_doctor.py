@@ -36,6 +36,11 @@ _USES = {
     "dask": "arrays larger than memory, clusters",
     "torch": "gradients of tensors",
     "jax": "gradients of JAX arrays",
+    "nnunet": "nnU-Net's resampling",
+    "monai": "MONAI's transforms",
+    "torchio": "TorchIO's transforms",
+    "nitransforms": "NiTransforms' chains of transforms",
+    "napari": "napari's layers",
     "bench": "benchmarks against other libraries",
 }
 _TOOLS = ("pocl", "intel", "test", "dev", "docs")  # not needed to use clvol; the first two show up as devices
