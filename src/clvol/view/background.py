@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextvars
 import logging
 import threading
@@ -13,7 +14,7 @@ from typing import Any, TypeAlias, TypeVar
 from clvol.base.checks import heard_by
 from clvol.view.protocol import Message
 
-__all__ = ["Background", "Key", "started"]
+__all__ = ["Background", "Key", "in_thread", "started"]
 
 Result = TypeVar("Result")
 _LOG = logging.getLogger("clvol.view")
@@ -37,6 +38,11 @@ def started(work: Callable[[], Result], name: str) -> Future[Result]:
 
     threading.Thread(target=run, name=name, daemon=True).start()
     return future
+
+
+async def in_thread(work: Callable[[], Result], name: str) -> Result:
+    """The result of work in a daemon thread, for an event loop."""
+    return await asyncio.wrap_future(started(work, f"clvol: {name}"))
 
 
 class Background:

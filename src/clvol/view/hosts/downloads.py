@@ -14,7 +14,7 @@ from pathlib import Path
 from aiohttp import web
 
 from clvol.base.errors import DataError
-from clvol.view.background import started
+from clvol.view.background import in_thread
 
 __all__ = ["Downloads", "sent"]
 
@@ -65,7 +65,7 @@ async def sent(request: web.BaseRequest, path: Path, headers: dict[str, str], st
         response.content_length = path.stat().st_size
         await response.prepare(request)
         with path.open("rb") as file:
-            while chunk := await asyncio.wrap_future(started(lambda: file.read(_CHUNK), "clvol: a file")):
+            while chunk := await in_thread(lambda: file.read(_CHUNK), "a file"):
                 async with asyncio.timeout(stuck):
                     await response.write(chunk)
         await response.write_eof()

@@ -9,6 +9,7 @@ import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +17,7 @@ from clvol.base.errors import ClvolError, DataError, OptionError
 from clvol.formats import raw, read_all
 from clvol.formats.guarded.limits import MORE
 from clvol.formats.table import FORMATS
-from clvol.view.background import started
+from clvol.view.background import in_thread
 from clvol.view.hosts.access import Refused
 from clvol.view.hosts.outbox import Limits
 
@@ -52,7 +53,7 @@ class Files:
 
     async def listed(self) -> dict[str, Any]:
         """The names of files that can be opened, and those that were opened last."""
-        names = [] if self._folder is None else await _in_thread(lambda: _below(self._folder))
+        names = [] if self._folder is None else await in_thread(partial(_below, self._folder), "a file")
         folder = None if self._folder is None else self._folder.name
         return {"folder": folder, "files": names, "recent": self._recent}
 
@@ -61,7 +62,7 @@ class Files:
         name = request.query.get("name", "")
         path = self._path_of(name)
         with self._one():
-            await _in_thread(lambda: _shown(view, path, name, f"clvol.read({str(path)!r})"))
+            await in_thread(lambda: _shown(view, path, name, f"clvol.read({str(path)!r})"), "a file")
         self._recent = [name, *(one for one in self._recent if one != name)][:_RECENT]
         return {"opened": name}
 
@@ -85,7 +86,7 @@ class Files:
             path = Path(folder).resolve() / name
             await self._saved(request, path, length)
             with _as_sent(path):
-                await _in_thread(lambda: _shown(view, path, name, f"clvol.read({name!r})"))
+                await in_thread(lambda: _shown(view, path, name, f"clvol.read({name!r})"), "a file")
         return {"opened": name}
 
     async def _saved(self, request: web.BaseRequest, path: Path, length: int) -> None:
@@ -102,7 +103,7 @@ class Files:
                 got += len(chunk)
                 if got > length:
                     raise Refused(400, "the file is longer than was said")
-                await _in_thread(lambda chunk=chunk: file.write(chunk))
+                await in_thread(partial(file.write, chunk), "a file")
         if got != length:
             raise Refused(400, "the file was cut off on its way")
 
@@ -165,7 +166,3 @@ def _below(folder: Path) -> list[str]:
         if len(names) >= _LISTED or visited >= _VISITED:
             break
     return names[:_LISTED]
-
-
-async def _in_thread(work: Any) -> Any:
-    return await asyncio.wrap_future(started(work, "clvol: a file"))

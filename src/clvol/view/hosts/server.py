@@ -28,7 +28,7 @@ from typing import Any, Self
 
 from clvol.base.checks import whole
 from clvol.base.errors import ClvolError, MissingDependencyError, OptionError
-from clvol.view.background import Result, started
+from clvol.view.background import in_thread, started
 from clvol.view.hosts.access import Access, Refused, is_any, is_loopback
 from clvol.view.hosts.assets import asset
 from clvol.view.hosts.files import Files
@@ -198,11 +198,6 @@ def said(error: BaseException) -> str:
 
 def _duration(seconds: float) -> str:
     return f"{seconds / 60:g} minutes" if seconds >= 60 else f"{seconds:g} s"
-
-
-async def in_thread(work: Callable[[], Result], name: str) -> Result:
-    """Run work in a daemon thread."""
-    return await asyncio.wrap_future(started(work, f"clvol: {name}"))
 
 
 # -- the server ------------------------------------------------------------------------------------------------
